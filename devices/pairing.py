@@ -12,13 +12,15 @@ from devices.sensor import DeviceError
 from fusion.body import Body
 from fusion.clocks import Clock, median_interval, nearest_of, with_partners
 from fusion.clocks.course import find_clock_course
-from fusion.clocks.search import candidates, find_clock_offset
+from fusion.clocks.search import COMPARED, FEWEST, agreement, candidates, find_clock_offset, is_better
 from fusion.pair_arrays import Pairs, View
 from fusion.support.large_arrays import stored
 
 ONE_RUN_NS = 60_000_000_000
 """Two sensors whose first frames arrived at most so far apart were recorded by one run of the program."""
 _BETTER, _ALIKE, _NAMED = 0.8, 1.1, 3  # of the distances of views at offsets that are named, and how many
+_JUMP, _MOST_JUMPS = 2.5, 8  # frame intervals, and jumps
+_CERTAIN, _FEWEST_NEW, _AS_WELL = 2.0, 12, 1.25  # standard errors, frames, and mean penalties
 _ONE_CLOCK = Clock()
 _GAP = 1.5
 """Frame intervals: if the nearest frame of the other recording is farther away, the other recording has a
@@ -169,6 +171,44 @@ def clock_in_question(body: Body, a: View, b: View) -> str:
         f"The views agree best with B's clock at {places}{instead}; they are too short, or too alike, to be "
         f"sure: `offset_ms={best[0][0] * 1e-6:.0f}` takes the first."
     )
+
+
+def jumps_closed(body: Body, a: View, b: View) -> tuple[View, View]:
+    """The person in all frames of two recordings, with times that go on where one clock jumps ahead.
+
+    A jump may be a pause, or a clock that was set. Where only one recording has it, the motion tells which.
+    """
+    views, jumps = [a, b], []
+    for side, (view, other) in enumerate(((a, b), (b, a))):
+        steps, usual = np.diff(view.time_ns), median_interval(view.time_ns)
+        for k in np.flatnonzero(steps > _JUMP * usual).tolist():
+            first, end = np.searchsorted(other.time_ns, view.time_ns[k : k + 2])
+            if end - first > _JUMP:
+                jumps.append((int(steps[k]) - usual, side, int(k) + 1))
+    least = _penalties(body, a, b) if jumps else np.zeros(0)
+    for longer_ns, side, k in sorted(jumps, reverse=True)[:_MOST_JUMPS]:
+        tried = list(views)
+        later = np.arange(len(views[side].time_ns)) >= k
+        tried[side] = views[side]._replace(time_ns=views[side].time_ns - longer_ns * later)
+        costs = _penalties(body, *tried)
+        if _agrees(costs, least):
+            views, least = tried, costs
+    return views[0], views[1]
+
+
+def _penalties(body: Body, a: View, b: View) -> NDArray[np.float64]:
+    """Of frames, where the registered views agree best; NaN where too little is seen."""
+    a, b = (view.chosen(np.flatnonzero(view.states.any(axis=1))) for view in (a, b))
+    if min(len(a.time_ns), len(b.time_ns)) < FEWEST:
+        return np.full(COMPARED, np.nan)
+    return agreement(body, a, b)[1]
+
+
+def _agrees(costs: NDArray[np.float64], before: NDArray[np.float64]) -> bool:
+    """Whether views agree better than before, or in more frames as well."""
+    more = int(np.isfinite(costs).sum() - np.isfinite(before).sum())
+    as_well = np.nanmean(costs) < _AS_WELL * np.nanmean(before)
+    return is_better(costs, before, _CERTAIN) or bool(more > _FEWEST_NEW and as_well)
 
 
 def clock_by_cable(

@@ -19,6 +19,7 @@ from devices.pairing import (
     clock_by_cable,
     clock_by_motion,
     clock_in_question,
+    jumps_closed,
     pair_views,
 )
 from devices.people.recorded_people import Follow, OneRecording, RecordedPeople, SeenPerson
@@ -356,6 +357,8 @@ def _going_on(a: OneRecording, b: OneRecording) -> tuple[OneRecording, OneRecord
     view_a, view_b = (
         read.people.view([read.people.choose_person(read.wanted, read.name, read.option)]) for read in reads
     )
+    if not (a.people.sets or b.people.sets):
+        return _without_jumps(reads, jumps_closed(a.people.body, view_a, view_b))
     joined = parts_joined(a.people.body, view_a, view_b, (a.people.sets, b.people.sets))
     if joined.unsure is not None:
         if a.people.crowded or b.people.crowded:
@@ -371,10 +374,8 @@ def _going_on(a: OneRecording, b: OneRecording) -> tuple[OneRecording, OneRecord
         read, by = reads[cut.side], f"{abs(by_ns) * 1e-9:.3f} s"
         if by_ns > 0:
             what = f"at least {by} are missing where the clock was set"
-        elif cut.certain:
-            what = f"{by} are too many where the clock was set"
         else:
-            what = f"the clock jumped by {by}, as one that is set; from there, the times go on"
+            what = f"{by} are too many where the clock was set"
         if not cut.certain or abs(by_ns) > 2 * median_interval(read.people.time_ns):
             lines[cut.side].append(f"{read.name}: by the movement, {what}.")
     read_a, read_b = (
@@ -382,6 +383,21 @@ def _going_on(a: OneRecording, b: OneRecording) -> tuple[OneRecording, OneRecord
         for read, times, told in zip(reads, joined.times, lines, strict=True)
     )
     return (read_a, read_b) if joined.moved else reads
+
+
+def _without_jumps(
+    reads: tuple[OneRecording, OneRecording], views: tuple[View, View]
+) -> tuple[OneRecording, OneRecording]:
+    """The recordings with the times of the person in `views`, and a line about a time that jumped ahead."""
+    closed = []
+    for read, view in zip(reads, views, strict=True):
+        by_ns = int(read.people.time_ns[-1] - view.time_ns[-1])
+        if by_ns:
+            jumped = f"the clock jumped by {by_ns * 1e-9:.3f} s, as one that is set"
+            line = f"{read.name}: by the movement, {jumped}; from there, the times go on."
+            read = _told(replace(read, people=read.people.at(view.time_ns)), line)
+        closed.append(read)
+    return closed[0], closed[1]
 
 
 def _told(read: OneRecording, line: str) -> OneRecording:

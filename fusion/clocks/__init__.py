@@ -123,8 +123,9 @@ def rhythm(a_ns: Times, b_ns: Times) -> tuple[float, bool]:
     middles = [float(np.median(skew)) for skew in skews]
     scatter = [float(np.median(np.abs(skew - middle))) for skew, middle in zip(skews, middles, strict=True)]
     first, second = np.argsort(scatter, kind="stable")[:2].tolist()
+    known = scatter[first] < _RHYTHM * scatter[second]
     even = scatter[first] < _EVEN * median_interval(a_ns)
-    return middles[first] if even else float("nan"), scatter[first] < _RHYTHM * scatter[second]
+    return middles[first] if known or even else float("nan"), known
 
 
 def with_partners(a_ns: Times, b_ns: Times) -> float:

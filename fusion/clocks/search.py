@@ -38,7 +38,7 @@ _LASTING_SD_NS = 8_000_000.0
 APART = 9  # grid steps between two peaks
 _COMMON_NS = 5_000_000_000  # at an offset beyond that: squats take 3 s, and their repetitions look alike
 _MOST_SD = 0.75  # of the longer interval, or of a grid step: where the parts of a recording contradict
-_COMPARED = 192  # frames
+COMPARED = 192  # frames
 FEWEST, _FEWEST_JOINTS = 24, 5
 _FFT = 1024  # a multiple of it has no large prime factors, with which a transform takes longer
 _FAR = 0.05  # metres: a joint's distance beyond this counts less and less
@@ -110,7 +110,7 @@ def agreement(body: Body, a: View, b: View) -> tuple[int, Array]:
 
 def placement_at(a: View, b: View) -> RigidTransform:
     """The placement ``a_from_b`` of two views."""
-    chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
+    chosen = np.linspace(0, len(a.time_ns) - 1, COMPARED).astype(np.int64)
     p, q = _tracked(a, chosen), _at_times(b, a.time_ns[None, chosen])
     R, t = robust_fits(p.reshape(1, -1, 3), q.reshape(1, -1, 3))
     return RigidTransform(R[0], t[0])
@@ -119,10 +119,10 @@ def placement_at(a: View, b: View) -> RigidTransform:
 def placed_costs(
     body: Body, own: View, other: View, other_from_own: RigidTransform, shifts_ns: NDArray[np.int64]
 ) -> Array:
-    """(K, _COMPARED) penalties of frames of a view, moved by K times, under one placement; NaN without the
+    """(K, COMPARED) penalties of frames of a view, moved by K times, under one placement; NaN without the
     other. They are of midpoints, which an exchange of left and right does not move."""
     left, right = body.midpoints
-    chosen = np.linspace(0, len(own.time_ns) - 1, _COMPARED).astype(np.int64)
+    chosen = np.linspace(0, len(own.time_ns) - 1, COMPARED).astype(np.int64)
     p = other_from_own.apply(_tracked(own, chosen))
     p = 0.5 * (p[:, left] + p[:, right])
     costs = []
@@ -166,7 +166,7 @@ def refined_offset(a: View, b: View, near_ns: int, base_ns: int, steps: int = _S
     step_ns = max(_STEP_NS, round(_STEP * max(Sampling.of(view.time_ns).interval_ns for view in (a, b))))
     offsets = near_ns + step_ns * np.arange(-steps, steps + 1)
     costs = frame_costs(a, b, offsets.tolist())
-    part = np.arange(_COMPARED) * _PARTS // _COMPARED
+    part = np.arange(COMPARED) * _PARTS // COMPARED
     best = _minimum(costs)
     others = np.array([_minimum(costs[:, part != k]) for k in range(_PARTS)])
     if not 0.0 < best < 2.0 * steps:
@@ -287,7 +287,7 @@ def _speed(time_ns: NDArray[np.int64], at: Array, sampling: Sampling) -> Array:
 
 
 def frame_costs(a: View, b: View, offsets_ns: Sequence[int]) -> Array:
-    """(K, _COMPARED) mean robust penalty of the joints of registered views at K offsets, by frames of A; NaN
+    """(K, COMPARED) mean robust penalty of the joints of registered views at K offsets, by frames of A; NaN
     without B."""
     penalty = np.log1p(_squared(a, b, offsets_ns) / _FAR**2)
     known = np.isfinite(penalty)
@@ -297,8 +297,8 @@ def frame_costs(a: View, b: View, offsets_ns: Sequence[int]) -> Array:
 
 
 def _squared(a: View, b: View, offsets_ns: Sequence[int]) -> Array:
-    """(K, _COMPARED, J) squared distances of the joints of registered views at K offsets."""
-    chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
+    """(K, COMPARED, J) squared distances of the joints of registered views at K offsets."""
+    chosen = np.linspace(0, len(a.time_ns) - 1, COMPARED).astype(np.int64)
     p = _tracked(a, chosen)
     if not offsets_ns:
         return np.zeros((0, *p.shape[:2]))
