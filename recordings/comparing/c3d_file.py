@@ -40,6 +40,8 @@ def read_c3d(file: BufferedReader) -> C3d:
     words = np.frombuffer(head[:24], f"{_ORDER[processor]}u2").tolist()
     count, analog, first, last, begin = (words[k] for k in (1, 2, 3, 4, 8))
     labels = _labels(file.read(_BLOCK * max(blocks, begin - head[0])), f"{_ORDER[processor]}i2")
+    if count == 0 or not labels:
+        raise RecordingError("it has no points, or does not name them")
     scale, rate = (float(_floats(head[at : at + 4], processor)[0]) for at in (12, 20))
     kind, width = (4 if scale < 0.0 else 2), 4 * count + analog
     begins, stated = _BLOCK * max(begin - 1, 0), last - first + 1
@@ -77,13 +79,14 @@ def _labels(section: bytes, integer: str) -> list[str]:
         own, name = section[at + 1] > 127, section[at + 2 : at + 2 + length].upper()
         at += 2 + length
         step = int.from_bytes(section[at : at + 2], "big" if integer[0] == ">" else "little")
+        end = at + step if step >= 2 else len(section)  # the last record may state no distance
         if own:
             groups[group] = name
         else:
-            texts[group, name] = section[at + 2 : at + step]
-        if length == 0 or step < 2:
+            texts[group, name] = section[at + 2 : end]
+        if length == 0:
             break
-        at += step
+        at = end
     labels = []
     for (group, name), text in sorted(texts.items(), key=lambda item: (len(item[0][1]), item[0][1])):
         of_points = groups.get(group) == b"POINT" and name.startswith(b"LABELS")

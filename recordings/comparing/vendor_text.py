@@ -57,6 +57,8 @@ def read_trc(path: object, file: TextIO) -> Read:
     tabs = "\t" if "\t" in heads[3] else None  # else spaces, between which no cell can be empty
     labels = [name.strip() for name in heads[3].split(tabs)[2:] if name.strip()]
     stated = dict(zip(*(line.split(tabs) for line in heads[1:3]), strict=False)).get("NumFrames", "").strip()
+    if not labels:
+        raise RecordingError(f"{path} has no points.")
     width, number = 2 + 3 * len(labels), 0
 
     def rows() -> Rows:
@@ -74,6 +76,8 @@ def read_trc(path: object, file: TextIO) -> Read:
     try:
         seconds, points = _table(rows(), 1, range(2, width, 3))
     except ValueError:
+        if number == 0:
+            raise RecordingError(f"{path} has no frames.") from None
         raise RecordingError(f"{path}, line {number}: not a row of numbers separated by tabs.") from None
     if stated.isdecimal() and len(points) < int(stated):
         raise RecordingError(f"{path} is cut off: it states {stated} frames and has {len(points)}.")
@@ -95,7 +99,7 @@ def _motive(rows: Rows) -> Read:
 def _nexus(rows: Rows) -> Read:
     """Sections follow one another; an empty row ends one."""
     next(row for row in rows if _stripped(row[:1]) == ["Trajectories"])
-    (rate, *_), names, axes, _ = (_stripped(next(rows)) for _ in range(4))
+    (rate, *_), names, axes, _ = [_stripped(next(rows)) for _ in range(4)]
     if not float(rate) > 0.0:
         raise ValueError(f"its rate is {rate}")
     begins = _begins(axes)
