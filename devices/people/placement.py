@@ -139,8 +139,7 @@ def moments(
 def one_movement(body: Body, p: Array, q: Array) -> RigidTransform | None:
     """The placement of the sensors that makes one movement of two views' joints; None if none does.
 
-    Left and right may be exchanged in some frames, as by a tracker that takes a back for a front. The mirror
-    image of somebody who walks leaves more than the whole variance.
+    Left and right may be exchanged in some frames, as by a tracker that takes a back for a front.
 
     Args:
         p, q: (T, J, 3) metres in each sensor's frame; NaN where unknown.

@@ -144,7 +144,8 @@ class Coach:
         self._moments: deque[_Moment] = deque()
         self._seen = np.zeros(len(body), dtype=np.bool_)  # joints that were ever seen
         self._mirrored = _Share(), _Share()
-        self._together = False  # whether both views ever saw the person at one time
+        self._together_at = -math.inf
+        self._alone: set[int] = set()  # views that saw the person since both did at one time
         self._seen_at, self._came_at = [-math.inf, -math.inf], [-math.inf, -math.inf]
         self._began: float | None = None
         self._calibration: Calibration | None = None
@@ -190,10 +191,12 @@ class Coach:
                 self._came_at[k] = time
             if skeleton is not None:
                 self._seen_at[k] = time
+                self._alone.add(k)
             views.append(self._view(came, skeleton, k, time))
         apart = error = math.nan
         if skeletons.a is not None and skeletons.b is not None:
-            self._together = True
+            self._together_at = time
+            self._alone.clear()
             codes = frame.fused.exchanged_a & WHOLE, frame.fused.exchanged_b & WHOLE
             self._recent.add(skeletons, codes)
             errors = now.calibration.depth_errors.tolist()
@@ -251,8 +254,8 @@ class Coach:
     def _views(self, frame: SessionFrame, now: Situation, time: float) -> Iterator[Finding]:
         """What is wrong with a view."""
         assert self._began is not None
-        if min(self._seen_at) > -math.inf:
-            yield from judge("unseen_together", float(self._together))
+        if len(self._alone) == 2 and time - self._together_at > _LATELY:
+            yield from judge("unseen_together", 0.0)
         for k, side in enumerate("AB"):
             view = (frame.pair.a, frame.pair.b)[k]
             skeleton = (frame.pair.skeletons.a, frame.pair.skeletons.b)[k]
@@ -361,7 +364,7 @@ class Coach:
         if not ring.is_at(at[0], at[2]):
             return replace(found, step=RING)
         if found.step == AIM and ring.away <= _AIMED_M and abs(angle - 90.0) <= _AIMED_DEG:
-            return replace(found, step=WALK if found.rule == "views" else "")  # B may have been moved
+            return replace(found, step="" if found.word == "usable" else WALK)  # B may have been moved
         return found
 
 

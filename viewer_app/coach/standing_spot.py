@@ -19,6 +19,7 @@ _TORSO_HEIGHT = 1.0  # metres above the floor
 _THERE = 0.4  # metres from the middle of the ring
 _TOES = 0.15  # metres that toes before the trunk look lower than the floor under it
 _ENOUGH = 0.5  # metres of margin: a step. With as much, nearer is better: depth is more accurate there.
+_TILTED = 20.0  # metres that a metre of a person beyond the upper or lower edge is worth
 _MARGIN = 0.01  # metres that a metre of margin is worth: it decides between places that are as near
 
 
@@ -49,8 +50,8 @@ def standing_spot(
     """Finds the nearest place with a step of margin, or the one with the largest margin.
 
     The limits of each sensor are its nearest and farthest distance, and the sides of the image for a person
-    with both arms out. Where head and feet are in both images as the sensors are tilted now, only such places
-    count: no sensor has to be tilted there.
+    with both arms out. Places with head and feet in both images, as the sensors are tilted now, come first:
+    no sensor has to be tilted there.
 
     Args:
         a_from_b: Transform K_A ← K_B; None if it is unknown, then only K_A counts.
@@ -72,9 +73,8 @@ def standing_spot(
         room = np.minimum(room, _room(middle, camera, farthest(body, camera)))
         upright = np.minimum(upright, _upright(feet, head, camera))
         away = np.maximum(away, middle[..., 2])
-    enough = room >= min(_ENOUGH, room.max())
-    whole = enough & (upright >= 0.0)
-    cost = np.where(whole if whole.any() else enough, away - _MARGIN * room, np.inf)
+    lacking = _TILTED * np.maximum(0.0, -upright)
+    cost = np.where(room >= min(_ENOUGH, room.max()), away - _MARGIN * room + lacking, np.inf)
     best = np.unravel_index(int(np.argmin(cost)), room.shape)
     return StandingSpot(float(x[best]), float(z[best]), float(room[best]), float(away[best]))
 

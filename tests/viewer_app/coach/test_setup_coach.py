@@ -200,7 +200,9 @@ def test_sensors_are_aimed_at_one_place_if_both_see_somebody_but_never_at_once(s
         pair = frame_pair(*(SensorFrame(time_ns, view) for view in views), "1", time_ns)
         found = coach.watch(fuse_one(fuser, pair), NOT_PLACED)
     told = {each.rule: each.step for each in found}
-    apart = all(map(any, zip(*seen, strict=True))) and (True, True) not in seen
+    later = len(seen) - next((k for k, both in enumerate(seen[::-1]) if all(both)), len(seen))
+    apart = all(map(any, zip((False, False), *seen[later:], strict=True)))
+    apart &= later == 0 or len(seen) - later > 3  # seconds since both saw somebody, and a tenth
     assert (told.get("unseen_together") == AIM) == apart
     assert not (apart and "unseen" in told)
 
@@ -318,11 +320,11 @@ def test_views_that_differ_are_told_while_the_calibration_is_refined(refined):
 
 @pytest.mark.parametrize(
     ("there", "angle", "step"),
-    [(False, 90.0, RING), (True, 62.0, AIM), (True, 118.0, AIM), (True, 90.0, WALK)],
+    [(False, 90.0, RING), (True, 62.0, AIM), (True, 118.0, AIM), (True, 90.0, "")],
 )
 def test_who_stands_in_the_ring_is_not_told_to_nor_are_aimed_sensors_aimed(there, angle, step):
     a_from_b = turned_around(angle)
-    really = replace(a_from_b, translation=a_from_b.translation + (0.15, 0.0, 0.0))
+    really = replace(a_from_b, translation=a_from_b.translation + (0.13, 0.0, 0.0))
     spot = standing_spot(a_from_b, (CAMERA, CAMERA), BODY.name, LEVEL_FLOOR)
     joints = standing(BODY)
     away = np.zeros(3) if there else np.array([0.6, 0.0, 0.0])
