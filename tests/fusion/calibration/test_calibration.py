@@ -8,6 +8,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from devices.recorded.two_recordings import RecordingChoice, read_two
 from devices.simulated.kinect import simulated_pair
 from fusion.body import AZURE_KINECT, BLAZEPOSE, BODIES, KINECT_V1, KINECT_V2
 from fusion.body import AZURE_KINECT as BODY
@@ -262,6 +263,18 @@ def test_provisional_bones_are_a_persons_though_a_view_exchanges_sides(first, ex
         calibrator.watch(pair)
         ratio = calibrator.calibration.bone_lengths[bones] / (size * KINECT_V2.nominal_lengths[bones])
         assert 0.6 < ratio.min() <= ratio.max() < 1.5
+
+
+@pytest.mark.parametrize("late", [-9, 0, 9])
+def test_movement_in_views_of_other_moments_is_not_accepted(late, shared):
+    """0.3 s apart R would be wrong by 8 to 13°."""
+    folder = shared / "real" / "kinect_v2_90deg_walk"
+    read = read_two(RecordingChoice(folder / "a.csv"), RecordingChoice(folder / "b.csv"))
+    pairs = [pair.skeletons for pair in read.pairing.pairs]
+    calibrator = Calibrator(KINECT_V2)
+    for now, other in zip(pairs[9:-9], pairs[9 + late : len(pairs) - 9 + late], strict=True):
+        calibrator.watch(SkeletonPair(now.a, other.b, now.time_ns))
+    assert calibrator.final == (late == 0)
 
 
 def test_a_person_who_shows_too_little_leaves_the_calibration_provisional():
