@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.clocks import Clock
-from fusion.clocks.search import frame_costs, is_better, refined_offset
+from fusion.clocks.search import frame_costs, is_better, mean_costs, refined_offset
 from fusion.pair_arrays import View
 from fusion.support.types import Array
 
@@ -112,8 +112,9 @@ def _grown(a: View, b: View, centre: int, span: int) -> Clock:
             offsets = (round(middle.offset_ns) + apart * np.arange(-_OFFSETS, _OFFSETS + 1)).tolist()
             tilted = replace(best, offset_ns=0.0, rate_ppm=rate).at(near.time_ns)
             costs = frame_costs(seen, near._replace(time_ns=near.time_ns + tilted), offsets)
-            k = int(np.argmin(np.nanmean(costs, axis=1)))
-            if np.nanmean(costs[k]) < np.nanmean(least):
+            means = mean_costs(costs)
+            k = int(np.argmin(means))
+            if means[k] < mean_costs(least[None])[0]:
                 least, best = costs[k], replace(best, offset_ns=float(offsets[k]), rate_ppm=rate)
         apart, step = apart // 2, 0.5 * step
     return best if is_better(least, flat, _CERTAIN) else replace(best, offset_ns=0.0, rate_ppm=0.0)
