@@ -254,7 +254,7 @@ class Coach:
     def _views(self, frame: SessionFrame, now: Situation, time: float) -> Iterator[Finding]:
         """What is wrong with a view."""
         assert self._began is not None
-        if len(self._alone) == 2 and time - self._together_at > _LATELY:
+        if not now.final and len(self._alone) == 2 and time - self._together_at > _LATELY:
             yield from judge("unseen_together", 0.0)
         for k, side in enumerate("AB"):
             view = (frame.pair.a, frame.pair.b)[k]
