@@ -118,11 +118,11 @@ PAIR = [str(ROOT / "examples" / "data" / name) for name in ("a.csv", "b.csv")]
 @pytest.mark.parametrize(
     ("what", "most_lines", "most_of_devices"),
     [
-        ("from fusion import Fuser", 7_030, 0),
+        ("from fusion import Fuser", 7_050, 0),
         ("from recordings import Session", 5_870, 5),
-        ("from recordings import fuse", 16_450, 25),
-        (RUN_FUSE.format(pair=PAIR), 24_900, 42),
-        ("import viewer_app.commands.live", 33_100, 58),
+        ("from recordings import fuse", 16_500, 25),
+        (RUN_FUSE.format(pair=PAIR), 24_950, 42),
+        ("import viewer_app.commands.live", 33_200, 58),
     ],
 )
 def test_who_reads_one_thing_need_not_read_all(what, most_lines, most_of_devices):
