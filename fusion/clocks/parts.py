@@ -34,7 +34,6 @@ _JUMP, _MOST = 2.5, 8  # frame intervals that may be a set clock, and how many a
 _REACH_NS = 30_000_000_000  # of what the times may lack
 _FINE_NS, _FINE = 8_333_333, 12  # steps of the last search
 _ELSEWHERE = 0.35  # of the way from the mean penalty of the longest piece to that of other moments
-_SOME = 0.25  # of a part's frames with partners that agree: then no clock was set
 _TOLD = 1.5  # times its penalty: if those of other moments are less, the movement tells nothing
 _BEFORE, _AFTER = -(1 << 62), 1 << 62
 
@@ -200,8 +199,7 @@ class _Parts:
         least = last + usual - first  # with which the times go on
         as_it_is, *others = gains(np.array([0, least, -2 * usual, 2 * usual]))
         nowhere = np.zeros_like(as_it_is)
-        partners = 0.9 if cut.certain else _SOME  # the other view may have a pause
-        good = np.count_nonzero(as_it_is) > partners * len(as_it_is) and is_better(as_it_is, nowhere)
+        good = np.count_nonzero(as_it_is) > 0.9 * len(as_it_is) and is_better(as_it_is, nowhere)
         if good and not (cut.certain or any(is_better(one, as_it_is) for one in others)):
             return 0, 0
         grid = np.arange(least - _REACH_NS * loose, _REACH_NS, GRID_NS)
